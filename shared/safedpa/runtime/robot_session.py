@@ -95,6 +95,7 @@ class RobotSession(GuardedSession[StateMessage]):
         """
         model = held.model if period is None else held.model.with_period(period)
         scene = scene_of(model, settings)
+        scene.prepare()
         filtering = SafetyFilter.for_model(model, settings, backup=scene.backup)
         calibration, longer = held.margin_over(model.period, settings)
         phased = None if before is None else MarginRamp(before, calibration.epsilon, settings.eta)

@@ -50,6 +50,9 @@ class AbstractScene(ABC):
     backup: Backup | None = None
     """The backup action at a state; None: the resting action of the settings."""
 
+    def prepare(self) -> None:
+        """Loads what is compiled of the barriers; it takes a tick and would delay the first decision."""
+
     @abstractmethod
     def of(self, state: StateMessage) -> AbstractBarrierSet | str:
         """Returns the barriers around this robot, or a description of what is wrong with the state."""

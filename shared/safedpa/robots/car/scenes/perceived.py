@@ -58,7 +58,9 @@ class CarScene(AbstractScene):
         """Cache keys of the barriers: the scene, and the position of the load."""
         self._barriers: AbstractBarrierSet = Barriers(())
         self._stack: AbstractBarrierSet = self._barriers
-        for pattern in shipped_rows.patterns():  # now: loading takes a tick and would delay the first decision
+
+    def prepare(self) -> None:  # noqa: D102
+        for pattern in shipped_rows.patterns():
             rows_of(pattern, shipped_rows.STATES).prepare()
         load_selection()
 
