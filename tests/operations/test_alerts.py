@@ -48,7 +48,7 @@ def test_a_healthy_robot_raises_no_concern() -> None:
 
 LOST = {
     "state": ("state_at", "alive, but sends no state"),
-    "verdict": ("verdict_at", "no verdict: the robot has no safety filter"),
+    "verdict": ("verdict_at", "no verdict, although the filter gets states"),
 }
 
 
@@ -62,6 +62,14 @@ def test_a_state_or_a_verdict_is_missed_after_a_second_and_a_half_or_five_period
     assert concerns(robot) == ([("trouble", sentence)] if lost else [])
     never = robot_of(state=None) if which == "state" else robot_of(verdict=None)
     assert concerns(never) == [("trouble", sentence)]
+
+
+def test_a_missing_verdict_has_its_reason() -> None:
+    robot = robot_of(state_at=NOW - 9.0, verdict_at=NOW - 9.0)
+    assert ("trouble", "no verdict: the filter gets no state") in concerns(robot)
+    robot = robot_of(verdict=None)
+    del robot.health["safety_filter"]
+    assert ("trouble", "no verdict: the robot has no safety filter") in concerns(robot)
 
 
 @pytest.mark.parametrize(

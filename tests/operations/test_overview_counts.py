@@ -3,11 +3,12 @@
 from typing import Any
 
 import pytest
-from tests.messages import health_of, state_of
+from tests.messages import health_of, stamp, state_of
 from tests.operations.conftest import LOOP
 
 from safedpa.bus import Bus, HealthMessage, MemoryBroker, MemoryTransport, ReceivedMessage
-from safedpa.bus.messages.topics import HEALTH, STATE
+from safedpa.bus.messages.messages import RosterEntry, RosterMessage
+from safedpa.bus.messages.topics import HEALTH, NO_ROBOT, ROSTER, STATE
 from safedpa.bus.monitor.fleet_state import FleetOverview, ServiceOverview, SlidingCounter
 from safedpa_services.command_line.status import document_of
 
@@ -166,6 +167,19 @@ def test_a_robots_own_heartbeat_adds_no_service_and_one_without_a_robot_no_robot
     listened.fleet.hear(ReceivedMessage(STATE, "q", state_of(epoch=7, tick=1), b"", "key", listened.now))
     assert (set(listened.fleet.robots), set(listened.fleet.services)) == ({"q", "r"}, {("filter", 1)})
     assert listened.fleet.refused == 0
+
+
+@pytest.mark.parametrize("robot", ["*", "r"])
+def test_what_arrives_while_nobody_listens_is_heard_in_its_order(robot: str) -> None:
+    listened = Listened(robot)
+    entries = (RosterEntry(kind="service", name="s"), RosterEntry(kind="service", name="silent"))
+    for _ in range(4):
+        roster = RosterMessage(**stamp(0), source="run", entries=entries)
+        listened.bus.publish(ROSTER, NO_ROBOT, roster)
+        listened.bus.publish(HEALTH, "r", beat(sent=listened.now), "s")
+        listened.now += 1.0
+    listened.fleet.listen(0.0)
+    assert [member.name for member in listened.fleet.roster.missing(listened.now)] == ["silent"]
 
 
 def test_a_listener_for_one_robot_also_hears_services_that_serve_none() -> None:

@@ -102,7 +102,7 @@ def _about_driving(robot: RobotOverview, now: float) -> Iterator[Alert]:
     if state is None or now - robot.state_at > timeout:
         yield Alert("trouble", "alive, but sends no state", name)
     if verdict is None or now - robot.verdict_at > timeout:
-        yield Alert("trouble", "no verdict: the robot has no safety filter", name, "safety_filter")
+        yield Alert("trouble", _why_no_verdict(robot, now, timeout), name, "safety_filter")
     else:
         yield from _about_verdict(robot, now)
     late = robot.recent_ticks.share("watchdog", now)
@@ -113,6 +113,15 @@ def _about_driving(robot: RobotOverview, now: float) -> Iterator[Alert]:
     if state is not None and state.collisions:
         sentence = f"{state.collisions} collision{'s' if state.collisions > 1 else ''}"
         yield Alert("attention", sentence, name, kind="collisions", size=state.collisions)
+
+
+def _why_no_verdict(robot: RobotOverview, now: float, timeout: float) -> str:
+    heard = robot.health.get("safety_filter")
+    if heard is None or now - heard[1] > SILENT_SECONDS:
+        return "no verdict: the robot has no safety filter"
+    if robot.state is None or now - robot.state_at > timeout:
+        return "no verdict: the filter gets no state"
+    return "no verdict, although the filter gets states"
 
 
 def _about_verdict(robot: RobotOverview, now: float) -> Iterator[Alert]:

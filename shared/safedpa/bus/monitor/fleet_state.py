@@ -324,12 +324,12 @@ class FleetOverview:
             time.sleep(min(rest, 0.05))
             if self.clock() - before > SILENT_SECONDS:
                 self.roster.excuse(self.clock())
-        for inbox in (self._inbox, self._fleet_wide):
-            for item in inbox.take(0.0) if inbox is not None else ():
-                if isinstance(item, ReceivedMessage):
-                    self.hear(item)
-                else:
-                    self.refused += 1
+        taken = [item for inbox in (self._inbox, self._fleet_wide) if inbox is not None for item in inbox.take(0.0)]
+        heard = [item for item in taken if isinstance(item, ReceivedMessage)]
+        self.refused += len(taken) - len(heard)
+        # In order of arrival: what is heard of a member counts from the roster on that lists it.
+        for item in sorted(heard, key=lambda item: item.at):
+            self.hear(item)
         self._forget()
 
     def hear(self, item: ReceivedMessage) -> None:
