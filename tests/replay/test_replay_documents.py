@@ -32,6 +32,7 @@ def test_the_document_of_a_replay_has_all_that_the_lines_say(capsys: pytest.Capt
     assert document == {
         "format": 1, "robot": "r1", "files": [BOX], "states": 120, "seconds": [0.0, 5.95], "agrees": True,
         "exact": True, "assumed": [], "findings": [], "not_recorded": [], "differences": [],
+        "braked_by_watchdog": 0,
     }  # fmt: skip
 
 

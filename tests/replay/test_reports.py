@@ -11,7 +11,7 @@ from safedpa.bus import StateMessage, VerdictMessage
 from safedpa.records import Finding
 from safedpa.replay.replay import Difference, Replay, ServiceReplay, UnknownStateSpan
 from safedpa.replay.report import document_of, lines_of, what_if_document, what_if_lines
-from safedpa.replay.tape import RobotTape, TickGap
+from safedpa.replay.tape import RecordedMessage, RobotTape, TickGap
 from safedpa.replay.what_if import DecisionPair, summary_of
 
 
@@ -100,11 +100,25 @@ def test_findings_gaps_and_assumptions_are_in_lines_and_document() -> None:
     assert document["assumed"] == assumed
 
 
+def test_the_counts_of_a_drive_leave_out_an_unknown_h_and_count_the_watchdog() -> None:
+    tape = tape_of()
+    tape.states[3, 5] = replace(state_of(5), applied_by="watchdog")
+    unknown = verdict_of(4, status="fallback", h_now=0.0, h_next=0.0)
+    for tick, verdict in enumerate((unknown, verdict_of(5), verdict_of(6, h_now=0.25, status="fallback")), 4):
+        tape.computed["safety_filter"].append(RecordedMessage(tick, verdict))
+    document = document_of(tape, replay_of(0), [], [])
+    assert document["verdicts"] == {"fallback": 2, "passed": 1}
+    assert (document["least_h_now"], document["braked_by_watchdog"]) == (0.25, 1)
+    lines = list(lines_of(tape, replay_of(0), [], []))
+    assert "  watchdog       1 of 3 periods without an action in time" in lines
+
+
 def test_the_document_of_a_replay_is_complete() -> None:
     """Three states at 2, 2.5 and 3 s; one service of three differs, and two fields in their last digits."""
     assert document_of(tape_of(), replay_of(1, differing=1, rounded=2), [], []) == {
         "format": 1, "robot": "r1", "files": ["a.mcap"], "states": 3, "seconds": [2.0, 3.0], "agrees": False,
         "exact": False, "assumed": [], "findings": [], "not_recorded": [], "verdicts": {}, "least_h_now": None,
+        "braked_by_watchdog": 0,
         "services": [
             {"service": name, "compared": {"latent": 5} if own else {}, "identical": {"latent": 5} if own else {},
              "differing": int(own), "rounded": 2 * own, "spans": [], "lost": 0}

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     "--out",
     type=PATH,
     metavar="FILE",
-    help="Write every tick to a .csv file, or the replayed messages to an .mcap file.",
+    help="Write the replayed messages to an .mcap file; with another model, eta or margin, every tick to a .csv file.",
 )
 @click.option("--rrd", type=PATH, metavar="FILE", help="Write the recording for the Rerun viewer.")
 @effects_option

@@ -66,8 +66,18 @@ def note_lines(tape: RobotTape, assumed: list[str]) -> Iterator[str]:
 def recorded_verdicts(tape: RobotTape) -> tuple[dict[str, int], float | None]:
     """Returns how many recorded verdicts have each status, and their smallest h now; None without a known h."""
     verdicts = [item.message for item in tape.computed["safety_filter"] if isinstance(item.message, VerdictMessage)]
-    known = [verdict.h_now for verdict in verdicts if isfinite(verdict.h_now)]
+    known = [verdict.h_now for verdict in verdicts if isfinite(verdict.h_now) and not _is_placeholder(verdict)]
     return dict(Counter(verdict.status for verdict in verdicts).most_common()), min(known, default=None)
+
+
+def braked_by_watchdog(tape: RobotTape) -> int:
+    """Returns in how many recorded periods no action arrived in time, so that the robot braked by itself."""
+    return sum(state.applied_by == "watchdog" for state in tape.states.values())
+
+
+def _is_placeholder(verdict: VerdictMessage) -> bool:
+    """Whether h could not be computed, such as before the first latent."""
+    return verdict.status == "fallback" and verdict.h_now == verdict.h_next == 0.0
 
 
 def _verdict_lines(tape: RobotTape) -> Iterator[str]:
@@ -75,6 +85,7 @@ def _verdict_lines(tape: RobotTape) -> Iterator[str]:
     if counts:
         known = "h not known" if least is None else f"smallest h_now {least:.3g}"
         yield f"  verdicts       {', '.join(f'{count} {status}' for status, count in counts.items())}; {known}"
+        yield f"  watchdog       {braked_by_watchdog(tape)} of {len(tape.states)} periods without an action in time"
 
 
 def _service_lines(part: ServiceReplay) -> Iterator[str]:
@@ -124,6 +135,7 @@ def document_of(tape: RobotTape, found: Replay, gaps: list[TickGap], assumed: li
         "seconds": [begin, end],
         "verdicts": counts,
         "least_h_now": least,
+        "braked_by_watchdog": braked_by_watchdog(tape),
         "agrees": found.agrees,
         "exact": found.exact,
         "assumed": assumed,

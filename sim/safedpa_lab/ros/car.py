@@ -13,6 +13,7 @@ import argparse
 import json
 import math
 import os
+import signal
 import sys
 import threading
 import time
@@ -115,6 +116,11 @@ class Car:
         for line in sys.stdin:
             self.obey(line.strip())
 
+    def end(self) -> None:
+        """Ends the drive, or does not begin it."""
+        self.ended = True
+        self.begun.set()
+
     def obey(self, word: str) -> None:
         """One of them."""
         if word == "go":
@@ -124,7 +130,7 @@ class Car:
         elif word == "rewind":
             self.rewound = True
         elif word == "end":
-            self.ended = True
+            self.end()
         elif word == "mark":
             self.marked = {"at": time.monotonic(), "moved": self.moved, "speed": abs(self.world.state[3])}
 
@@ -224,24 +230,39 @@ def blind_policy(state: tuple[float, float, float, float], goal: tuple[float, fl
     return 1.5, max(-0.3, min(0.3, bearing))
 
 
+_OPTIONS = {
+    "straight": "the policy drives by itself, past any filter",
+    "no-policy": "no policy: a person or another program publishes on /drive_in",
+}
+_TIMES = {
+    "freeze-after": "end the odometry after so many seconds",
+    "policy-ends": "end the policy after so many seconds",
+    "rewind-after": "let the clock jump back after so many seconds",
+}
+
+
 def _main() -> None:
-    """One car."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("port", type=int)
-    parser.add_argument("seconds", type=float)
-    parser.add_argument("seed", type=int)
-    for name in ("straight", "no-policy"):
-        parser.add_argument(f"--{name}", action="store_true")
-    for name in ("freeze-after", "policy-ends", "rewind-after"):
-        parser.add_argument(f"--{name}", type=float, default=0.0)
-    parser.add_argument("--speed", type=float, default=math.inf)
+    """One car; Ctrl-C ends its drive."""
+    parser = argparse.ArgumentParser(description="A simulated car that speaks ROS 2. It drives once you type go.")
+    parser.add_argument("port", type=int, help="TCP port of the robot's router")
+    parser.add_argument("seconds", type=float, help="length of the drive")
+    parser.add_argument("seed", type=int, help="seed of the scene; the robot file needs the same")
+    for name, what in _OPTIONS.items():
+        parser.add_argument(f"--{name}", action="store_true", help=what)
+    for name, what in _TIMES.items():
+        parser.add_argument(f"--{name}", type=float, default=0.0, metavar="S", help=what)
+    parser.add_argument("--speed", type=float, default=math.inf, help="the most that the policy asks for [m/s]")
     found = Car(parser.parse_args())
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: found.end())
     threading.Thread(target=found.listen, daemon=True).start()
     sys.stdout.write("there\n")
     sys.stdout.flush()
     found.begun.wait()
-    sys.stdout.write(json.dumps(found.run()) + "\n")
+    driven = found.run()
+    sys.stdout.write(json.dumps(driven) + "\n")
     sys.stdout.flush()
+    sys.stderr.write(f"collisions: {driven['collisions']}; goals: {driven['reached']}\n")
     os._exit(0)
 
 

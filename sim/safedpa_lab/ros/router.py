@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 import threading
 
@@ -10,9 +11,11 @@ from safedpa.bus.transport.zenoh import open_session, zenoh_session_configuratio
 
 def _main() -> None:
     """Passes on until it is killed."""
+    parser = argparse.ArgumentParser(description="A Zenoh router on this machine, as rmw_zenohd is one.")
+    parser.add_argument("port", type=int, help="TCP port to listen on")
     settings = {
         "mode": "router",
-        "listen/endpoints": [f"tcp/127.0.0.1:{int(sys.argv[1])}"],
+        "listen/endpoints": [f"tcp/127.0.0.1:{parser.parse_args().port}"],
         "scouting/multicast/enabled": False,
     }
     with open_session(zenoh_session_configuration(settings)):
