@@ -15,8 +15,9 @@ EXPERIMENTS = (
         name="soak",
         help="""Run a fleet for an hour with its dashboard open in a browser.
 
-    Measures the memory of each process and of the page, and the growth of the files. Exit code 1 if a limit is
-    exceeded, a process restarts or a robot collides. A run of less than an hour is extrapolated to an hour, which
+    Measures the memory of each process and of the page, and the growth of the files. Exit code 1 if a process grows
+    by more than 5 MB after ten minutes, or the browser takes more than 1 GB, or the dashboard's file grows faster than
+    the recording, a process restarts or a robot collides. A run of less than an hour is extrapolated to an hour, which
     the report states. Needs Chromium.""",
         run=f"{__name__}.soak:run",
         parameters=(
