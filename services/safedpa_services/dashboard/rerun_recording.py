@@ -75,8 +75,8 @@ _PANES = (
 )
 
 APPLICATION = "safedpa"
-SERVER_MEMORY = "32MB"
-"""Data that a viewer which opens later gets: over a minute of three robots. The panes show 20 s."""
+SERVER_MEMORY = "8MB"
+"""Data that a viewer which opens later gets: half a minute of three robots. The panes show 20 s."""
 _FLUSH_SECONDS = 1.0
 _BATCH_SECONDS = 0.4
 """Rows of one path are collected for this time [s] before they go to the viewers."""

@@ -1,8 +1,14 @@
 // Watches the viewer from outside. A browser that draws more slowly than data arrive falls behind and keeps what it has
 // not drawn: the page then says so, and is loaded again before its memory grows without a limit. It begins with the newest
 // data.
-if (location.search.includes("proxy")) {  // a recording that is read once does not fall behind
-  const LARGEST_BYTES = 200e6, LARGEST_SLOW_BYTES = 150e6, LOOK_MS = 5000, FEWEST_FRAMES = 15;
+const PAUSE_MS = 4000;
+if (sessionStorage.getItem("pause")) {  // without a pause the old page's memory is still in use when this one loads
+  sessionStorage.removeItem("pause");
+  window.stop();
+  document.documentElement.innerHTML = "<body>The viewer is loaded again, with the newest data.</body>";
+  setTimeout(() => location.reload(), PAUSE_MS);
+} else if (location.search.includes("proxy")) {  // a recording that is read once does not fall behind
+  const LARGEST_BYTES = 260e6, LARGEST_SLOW_BYTES = 235e6, LOOK_MS = 5000, FEWEST_FRAMES = 15;
   let memory = null, frames = 0, slow = 0;
   const keep = (found) => { memory = (found.instance || found).exports.memory; return found; };
   for (const name of ["instantiate", "instantiateStreaming"]) {
@@ -17,9 +23,12 @@ if (location.search.includes("proxy")) {  // a recording that is read once does 
   setInterval(() => {
     slow = frames < FEWEST_FRAMES && !document.hidden ? slow + 1 : 0;
     frames = 0;
-    // A slow browser reads what has waited for it at once: 180 MB were measured.
+    // A slow browser reads what has waited for it at once: 30 MB were measured.
     const largest = slow > 1 ? LARGEST_SLOW_BYTES : LARGEST_BYTES;
-    if (memory !== null && memory.buffer.byteLength > largest) location.reload();
+    if (memory !== null && memory.buffer.byteLength > largest) {
+      sessionStorage.setItem("pause", "1");
+      location.reload();
+    }
     if (slow > 1) document.body.append(notice); else notice.remove();
   }, LOOK_MS);
 }

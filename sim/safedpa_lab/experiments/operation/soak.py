@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -166,18 +166,8 @@ def _browser(addresses: Sequence[str]) -> Iterator[int]:
         for address in addresses:
             _open(browser.new_page(viewport={"width": 1400, "height": 900}), address)
         (driver, *_) = set(_children(os.getpid())) - before
-        _make_way(driver)
         yield driver
         browser.close()
-
-
-def _make_way(driver: int) -> None:
-    """Gives the browser, which draws in software here, the lowest priority: usually it runs on another computer."""
-    for child in _children(driver):
-        with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, child, 19)
-            Path(f"/proc/{child}/autogroup").write_text("19")
-        _make_way(child)
 
 
 def _open(page: Page, address: str) -> None:
