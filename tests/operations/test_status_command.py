@@ -4,6 +4,8 @@ import json
 
 import pytest
 
+from safedpa.bus.monitor.fleet_state import FleetOverview
+from safedpa.bus.service.process import StopSignal
 from safedpa_services.command_line.group import safedpa
 
 NO_ONE = ("--fleet", "a-fleet-without-robots", "--connect")
@@ -65,3 +67,21 @@ def test_bad_options_are_refused_in_one_line(arguments, reported, capsys):
     errors = capsys.readouterr().err
     assert reported in errors
     assert errors.count("\n") == 1
+
+
+def test_watching_into_a_file_writes_one_table_after_the_other(
+    empty_bus: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class TwoTurns(StopSignal):
+        turns = iter((False, False, True))
+
+        def __call__(self) -> bool:
+            return next(self.turns)
+
+        def listen_to_signals(self) -> None:
+            pass
+
+    monkeypatch.setattr("safedpa.bus.service.process.StopSignal", TwoTurns)
+    monkeypatch.setattr(FleetOverview, "listen", lambda _fleet, _wait: None)
+    assert run("status", *NO_ONE, empty_bus, "--watch") == 1
+    assert capsys.readouterr().out.count("no process found for 0 s") == 2

@@ -7,6 +7,7 @@ import json
 import re
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 
 _REDRAW_SECONDS = 0.5
+_REPEAT_SECONDS = 5.0
+"""s from table to table in a file."""
 _FEWEST_COLUMNS = 80
 
 
@@ -101,7 +104,7 @@ def _write_svg(drawn: Console, title: str, picture: Path) -> None:
 
 
 def _watch(fleet: FleetOverview) -> bool:
-    """Draws until Ctrl-C; returns whether everything was healthy at the last update."""
+    """Draws until Ctrl-C, into a file one table after the other; returns whether everything was healthy at the end."""
     from rich.live import Live
     from rich.text import Text
 
@@ -111,18 +114,24 @@ def _watch(fleet: FleetOverview) -> bool:
 
     stop, console, healthy = StopSignal(), terminal(), False
     stop.listen_to_signals()
-    with Live(console=console, auto_refresh=False, screen=console.is_terminal, vertical_overflow="crop") as live:
+    drawn = console.is_terminal
+    with (
+        Live(console=console, auto_refresh=False, screen=True, vertical_overflow="crop")
+        if drawn
+        else nullcontext() as live
+    ):
         while not stop():
-            fleet.listen(_REDRAW_SECONDS)
+            fleet.listen(_REDRAW_SECONDS if drawn else _REPEAT_SECONDS)
             document = document_of(fleet)
             healthy = document["healthy"]
-            if fleet.is_empty:
-                waited = time.monotonic() - fleet.since
-                live.update(Text(f"fleet '{fleet.bus.fleet}': no process found for {waited:.0f} s"), refresh=True)
+            table: Any = Text(f"fleet '{fleet.bus.fleet}': no process found for {time.monotonic() - fleet.since:.0f} s")
+            if not fleet.is_empty:
+                height = console.height if drawn else 0
+                table = SanitizedRenderable(render_status_table(document, console.width, height))
+            if live is None:
+                console.print(table)
             else:
-                live.update(
-                    SanitizedRenderable(render_status_table(document, console.width, console.height)), refresh=True
-                )
+                live.update(table, refresh=True)
     return healthy
 
 
