@@ -276,6 +276,8 @@ class Remainder:
     """Its standard errors over independent blocks."""
     noise_by_state: tuple[float, ...] = ()
     """``noise_share`` of each state."""
+    persistence_by_state: tuple[float, ...] = ()
+    """Correlation of each state's residual from one compared row to the next: near 1 for motion that is missing."""
     sentence: str = ""
     """Size and place of what neither noise nor a disturbance from outside explains; empty if they explain it."""
 
