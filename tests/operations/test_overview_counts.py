@@ -170,7 +170,7 @@ def test_a_robots_own_heartbeat_adds_no_service_and_one_without_a_robot_no_robot
 
 
 @pytest.mark.parametrize("robot", ["*", "r"])
-def test_what_arrives_while_nobody_listens_is_heard_in_its_order(robot: str) -> None:
+def test_messages_of_a_pause_count_in_order_of_arrival(robot: str) -> None:
     listened = Listened(robot)
     entries = (RosterEntry(kind="service", name="s"), RosterEntry(kind="service", name="silent"))
     for _ in range(4):

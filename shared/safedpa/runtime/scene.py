@@ -50,7 +50,7 @@ class AbstractScene(ABC):
     backup: Backup | None = None
     """The backup action at a state; None: the resting action of the settings."""
 
-    def prepare(self) -> None:
+    def prepare(self) -> None:  # noqa: B027 - optional
         """Loads what is compiled of the barriers; it takes a tick and would delay the first decision."""
 
     @abstractmethod
