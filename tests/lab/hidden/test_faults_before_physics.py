@@ -1,5 +1,6 @@
 """A fault of the data is found by the model's own prediction before any effect is tried, and not in a good log."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ import pytest
 from safedpa.diagnosis.fit.data_checks import PreparedRuns, check_data_sufficiency, data_at_horizon, prepare_runs
 from safedpa.dynamics import load_model
 from safedpa.dynamics.user_files import load_user_file_everywhere
+from safedpa.effects import Context, Parameter, RateEffect, Stage
+from safedpa.effects.library import REGISTERED
 from safedpa.records import Run, load_run
 from safedpa_lab.hidden import cases_of
 from safedpa_lab.hidden import write_case as write_hidden
@@ -55,6 +58,32 @@ def test_a_fault_of_a_channel_is_named_and_no_effect_is_tried(
         assert seconds == pytest.approx(truth.size, rel=0.3)
     shooting = data_at_horizon(found.runs, found.seconds).shooting
     assert check_data_sufficiency(shooting, found.runs, runs).wrong
+
+
+class Diverging(RateEffect):
+    """An effect whose predictions overflow at every size that is tried."""
+
+    name = "diverging"
+    robot = "own_joint"
+    stage = Stage.RESISTANCE
+    equation = "d(rate)/dt += exp(size rate^2)"
+    parameters = (Parameter("size", "s2/rad2", 0.0, 1e6, 1e3),)
+    signature = "none"
+    source = "a user's mistake"
+
+    def modify(self, rates: Mapping[str, Any], parameters: Mapping[str, Any], context: Context) -> dict[str, Any]:
+        speed = context.state["rate"]
+        return {**rates, "rate": rates["rate"] + context.operations.exp(parameters["size"] * (1.0 + speed * speed))}
+
+
+def test_an_effect_that_diverges_does_not_hide_a_drifting_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load_user_file_everywhere(Path(models.__file__))
+    monkeypatch.setitem(REGISTERED, ("own_joint", "diverging"), Diverging())
+    log, _ = faulty_log(FAULTS["commands_drift"], "own_joint", 79000)
+    found, _ = prepared(tmp_path, "own_joint", log)
+    assert "clock_drift" in kinds(found)
 
 
 @pytest.mark.parametrize(

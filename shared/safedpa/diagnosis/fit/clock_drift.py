@@ -109,7 +109,9 @@ def _effects_of_library(model: PhysicsModel, windows: Windows, residual: FloatAr
         starts = initial_values(fitted_at_period)
         for index in np.unique(np.linspace(0, len(starts) - 1, _SIZES_OF_EFFECT).astype(np.int64)):
             found.append(_residual_of(with_effect_at(model, fitted_at_period, starts[index]), windows) - residual)
-    return np.stack(found, axis=-1) if found else np.zeros((*residual.shape, 0))
+    columns = np.stack(found, axis=-1) if found else np.zeros((*residual.shape, 0))
+    # An effect that diverges somewhere is left out, so that its windows remain.
+    return np.asarray(columns[..., np.isfinite(columns[np.isfinite(residual).all(axis=1)]).all(axis=(0, 1))])
 
 
 def _channels_of(system: System) -> Iterator[_Channels]:
