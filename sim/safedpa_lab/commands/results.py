@@ -20,7 +20,7 @@ _MOST_NAMED = 5
 
 @command.command(name="check")
 @click.argument("folder", type=click.Path(path_type=Path), default=Path("docs/evidence/results"))
-@click.option("--strict", is_flag=True, help="exit with 1 if a result is older than its code, or has no provenance")
+@click.option("--strict", is_flag=True, help="exit with 1 if a result is not made by the current code")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 def _check(folder: Path, strict: bool, as_json: bool) -> int:
     """Which results are older than the code that made them.
@@ -42,6 +42,10 @@ def _check(folder: Path, strict: bool, as_json: bool) -> int:
                 more = len(each.changed) - _MOST_NAMED
                 rest = f" and {more} more" if more > 0 else ""
                 click.echo(f"{'':34}differ: {', '.join(each.changed[:_MOST_NAMED])}{rest}")
-        reported = sum(not each.changed and each.rooms > 0 for each in found)
+        reported = sum(each.is_current for each in found)
         click.echo(f"{reported} of {len(found)} were made by the current code")
-    return int(strict and any(each.changed or not each.rooms for each in found))
+        dated = [each for each in found if each.date]
+        if dated:
+            oldest = min(dated, key=lambda each: each.date or "")
+            click.echo(f"the oldest is {oldest.name}, of {(oldest.date or '')[:10]}")
+    return int(strict and not all(each.is_current for each in found))

@@ -10,7 +10,7 @@ from typing import Any
 
 from safedpa.errors import InputError
 from safedpa_lab.provenance.code import digests
-from safedpa_lab.provenance.record import KEY
+from safedpa_lab.provenance.record import CONTENT, KEY, content_digest
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,19 @@ class Standing:
     """Packages whose code or data has changed since."""
     rooms: int
     """Number of packages that its code uses; 0 if it was not recorded."""
+    edited: bool = False
+    """Whether it was edited since it was made."""
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the current code made it, and nobody edited it."""
+        return self.rooms > 0 and not self.changed and not self.edited
 
     @property
     def reported(self) -> str:
-        """As text: current, older in a number of packages, or unknown."""
+        """As text: current, older in a number of packages, edited, or unknown."""
+        if self.edited:
+            return "edited since it was made"
         if not self.rooms:
             return "made before provenance was recorded"
         if not self.changed:
@@ -63,7 +72,8 @@ def _standing(name: str, document: Any) -> Standing:
     now = digests(module) if isinstance(module, str) and then else {}
     changed = tuple(sorted(room for room in {*then, *now} if then.get(room) != now.get(room)))
     reported = {key: _text(retained.get(key, document.get(key))) for key in ("command", "date", "commit")}
-    return Standing(name, **reported, changed=changed, rooms=len({*then, *now}))
+    edited = CONTENT in retained and retained[CONTENT] != content_digest(document)
+    return Standing(name, **reported, changed=changed, rooms=len({*then, *now}), edited=edited)
 
 
 def _table(value: Any) -> dict[str, Any]:

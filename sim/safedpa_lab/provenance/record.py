@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -17,11 +18,12 @@ from typing import Any
 import click
 
 import safedpa
+from safedpa.errors import InputError
 from safedpa.records.writers.tables import atomic_path
 from safedpa_lab.provenance.code import digests
 
-KEY = "provenance"
-"""Of the table that a file of results holds."""
+KEY, CONTENT = "provenance", "content"
+"""Of the table that a file of results holds, and in it of the digest of the whole file."""
 
 _PACKAGES = ("numpy", "piqp", "pymunk", "torch")
 _ELSEWHERE = (
@@ -39,8 +41,30 @@ def write_result(path: Path, result: Mapping[str, Any]) -> None:
     Values that are not finite become null, which JSON lacks: hours of work are not lost for one number.
     """
     document = _plain({**result, KEY: provenance()})
+    document[KEY][CONTENT] = content_digest(document)
     with atomic_path(path) as unfinished:
         unfinished.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def content_digest(document: Mapping[str, Any]) -> str:
+    """Returns a digest of everything in a document of results but itself: what was edited later has another one."""
+    retained = {name: value for name, value in document[KEY].items() if name != CONTENT}
+    text = json.dumps({**document, KEY: retained}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def require_same_maker(path: Path, document: Mapping[str, Any]) -> None:
+    """Raises InputError unless this command and today's code made a document, and nobody edited it since.
+
+    Otherwise an experiment that continues it would give the cases of other code its own provenance.
+    """
+    then, now = document.get(KEY), provenance()
+    if not isinstance(then, dict) or then.get(CONTENT) != content_digest(document):
+        raise InputError(f"{path}: has no provenance, or was edited since it was made; name a new file")
+    if then["code"] != now["code"]:
+        raise InputError(f"{path}: its cases were made by other code than today's; name a new file")
+    if then["command"] != now["command"]:
+        raise InputError(f"{path}: was made by '{then['command']}', not by '{now['command']}'; name a new file")
 
 
 def _plain(value: Any) -> Any:

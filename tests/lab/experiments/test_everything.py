@@ -20,7 +20,7 @@ from safedpa_lab.commands.results import command as results
 from safedpa_lab.experiments.run_all import ELSEWHERE, PARTS, Part, chosen, make
 from safedpa_lab.provenance import code, record
 from safedpa_lab.provenance.check import standings
-from safedpa_lab.provenance.record import KEY, command_line, write_result
+from safedpa_lab.provenance.record import CONTENT, KEY, command_line, content_digest, write_result
 from safedpa_services.command_line.group import safedpa
 
 QUICK = Part("controllers", 2, "controllers --seeds 1 --controller goal_seeker", "--seconds 1")
@@ -190,6 +190,7 @@ def test_the_check_names_the_package_that_has_changed(retained: Path) -> None:
     path = retained / "theory.json"
     document = json.loads(path.read_text())
     document[KEY]["code"]["safedpa.safety"] = "0" * 12
+    document[KEY][CONTENT] = content_digest(document)
     path.write_text(json.dumps(document))
     (then,) = standings(retained)
     assert then.changed == ("safedpa.safety",)
@@ -197,6 +198,28 @@ def test_the_check_names_the_package_that_has_changed(retained: Path) -> None:
     shown = CliRunner().invoke(results, ["check", str(retained), "--strict"], standalone_mode=False)
     assert "differ: safedpa.safety" in shown.output
     assert shown.return_value == 1
+
+
+@pytest.mark.parametrize("place", ["figure", "command", "code"])
+def test_a_result_that_was_edited_is_not_called_current(retained: Path, place: str) -> None:
+    path = retained / "theory.json"
+    document = json.loads(path.read_text())
+    if place == "figure":
+        document["seed"] = 5
+    elif place == "command":
+        document[KEY]["command"] += " --seed 5"
+    else:
+        document[KEY]["code"] = dict(document[KEY]["code"], **{"safedpa.safety": "0" * 12})
+    path.write_text(json.dumps(document))
+    (found,) = standings(retained)
+    assert (found.reported, found.is_current) == ("edited since it was made", False)
+    assert CliRunner().invoke(results, ["check", str(retained), "--strict"], standalone_mode=False).return_value == 1
+
+
+def test_the_check_names_the_oldest_result(retained: Path) -> None:
+    (retained / "old.json").write_text('{"date": "2026-11-21", "rows": []}')
+    shown = CliRunner().invoke(results, ["check", str(retained)], standalone_mode=False)
+    assert "the oldest is old.json, of 2026-11-21" in shown.output
 
 
 def test_a_result_without_provenance_is_not_called_current(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from safedpa_lab.hidden import Case, truth_of
 from safedpa_lab.hidden.case import TURNS_LESS, equals_of
 from safedpa_lab.hidden.judge import Found, Outcome, judged
 from safedpa_lab.hidden.towing import turning_share
+from safedpa_lab.provenance.record import CONTENT, KEY, content_digest
 
 DRAG = {"quadratic_drag": {"coefficient": 0.12}}
 
@@ -195,6 +196,30 @@ def test_an_interrupted_experiment_goes_on(tmp_path, monkeypatch):
     assert (retained, [row["cases"] for row in more["suites"]]) == (more, [3, 3])
     again = hidden_effects_experiment(["none"], 3, 3, processes=1, record=path)
     assert (again["cases"], again["seeds"]) == (more["cases"], [3])
+
+
+@pytest.mark.parametrize(
+    ("change", "notice"),
+    [
+        ({"code": {"safedpa.safety": "0" * 12}}, "made by other code than today's"),
+        ({"command": "safedpa experiment hidden-effects --seed 5"}, "was made by"),
+        ({"content": "0" * 16}, "was edited since it was made"),
+    ],
+)
+def test_cases_of_other_code_or_another_command_are_not_continued(tmp_path, change, notice):
+    path = tmp_path / "record.json"
+    write_document(document_of([DRAG_RECORD], [7]), path)
+    document = json.loads(path.read_text())
+    document[KEY] |= change
+    if "content" not in change:
+        document[KEY][CONTENT] = content_digest(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=notice):
+        read_outcomes(path)
+    del document[KEY]
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match="has no provenance"):
+        read_outcomes(path)
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"experiment": "car"}', '{"experiment": "hidden-effects", "cases": []}'])

@@ -32,7 +32,7 @@ from safedpa_lab.experiments.diagnosis.diagnosing import diagnosed, oracle_error
 from safedpa_lab.experiments.record import Options, ReportProgress, Result, silent
 from safedpa_lab.hidden import SUITES, Case, Log, cases_of, write_case, write_cases
 from safedpa_lab.hidden.judge import Found, Outcome, judged
-from safedpa_lab.provenance.record import write_result
+from safedpa_lab.provenance.record import require_same_maker, write_result
 
 
 def summary(suites: Iterable[str], outcomes: Sequence[Outcome]) -> dict[str, Any]:
@@ -123,18 +123,23 @@ def write_document(document: Mapping[str, Any], path: Path) -> None:
 
 
 def read_outcomes(path: Path, experiment: str = "hidden-effects") -> tuple[list[Outcome], list[int]]:
-    """The cases and seeds of a record, none of one that is not there yet. Raises InputError for another document."""
+    """The cases and seeds of a record, none of one that is not there yet.
+
+    Raises InputError for another document, and for cases of another command or of other code.
+    """
     if not path.exists():
         return [], []
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         if (document["experiment"], document.get("format")) != (experiment, _FORMAT):
             raise KeyError("format")
-        return [_read_outcome(row) for row in document["cases"]], list(document["seeds"])
+        outcomes, seeds = [_read_outcome(row) for row in document["cases"]], list(document["seeds"])
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{path}: got something else than a record of this experiment ({error}); name a new file"
         ) from error
+    require_same_maker(path, document)
+    return outcomes, seeds
 
 
 def _read_outcome(row: Mapping[str, Any]) -> Outcome:
