@@ -192,7 +192,7 @@ def is_made(part: Part, out: Path, account: Mapping[str, Any], *, small: bool) -
     if not isinstance(reported, dict) or reported.get("exit_code") != 0 or reported.get("small") is not small:
         return False
     own = (found for found in standings(path.parent) if found.name == path.name)
-    return path.is_file() and all(found.rooms > 0 and not found.changed for found in own)
+    return path.is_file() and all(found.is_current for found in own)
 
 
 def make(
