@@ -73,9 +73,9 @@ _RATIO, _SURE_RATIO, _ERROR_RATIO = 2.0, 4.5, 0.02
 _LARGE, _MOSTLY_NOISE = 0.15, 0.3
 # The same of one state, with effects or without, and the correlation of its residual from one compared row to the next:
 # noise that the sensor has filtered, as the velocities of falling balls, has at most 0.65 and is no missing effect.
-# After all effects of its logs were found, a real car had at most 0.24. A robot of one state has nothing to compare
+# After all effects of four logs were found, a real car had at most 0.15. A robot of one state has nothing to compare
 # with, and what no library explains of a real one may be larger (tanks: 0.32).
-_LARGE_IN_STATE, _PERSISTENT = 0.25, 0.7
+_LARGE_IN_STATE, _PERSISTENT = 0.17, 0.7
 # The error of one state that what depends on the drive has to make, and its part of the first error where effects were
 # found: of a fast servo with nothing hidden, whose commands change between the rows, it was 0.012.
 _SIZE_IN_STATE, _PART_IN_STATE = 0.02, 0.25
