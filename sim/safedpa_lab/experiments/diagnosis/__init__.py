@@ -139,7 +139,7 @@ EXPERIMENTS = (
 
     With --horizons, each case is diagnosed for five horizons in one process, and only their agreement is reported.
 
-    With the same --out, an interrupted run continues; other suites and seeds may be added to it.""",
+    With the same --out, an interrupted run of the same command and code continues.""",
         run=f"{__name__}.hidden_effects:run",
         parameters=(
             integer("--cases", 48, "per suite", least=1),
@@ -220,7 +220,7 @@ EXPERIMENTS = (
     robots has one log, the others three. own_one, own_two: so many hidden effects. own_none: nothing hidden.
     own_outside: an effect that no library has, which has to be reported as unexplained.
 
-    With the same --out, an interrupted run continues; other suites and seeds may be added to it.""",
+    With the same --out, an interrupted run of the same command and code continues.""",
         run=f"{__name__}.own_robots:run",
         parameters=(
             integer("--cases", 20, "per suite", least=1),
