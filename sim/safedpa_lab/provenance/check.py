@@ -30,7 +30,7 @@ class Standing:
 
     @property
     def is_current(self) -> bool:
-        """Whether the current code made it, and nobody edited it."""
+        """Whether the current code made it, and it was not edited since."""
         return self.rooms > 0 and not self.changed and not self.edited
 
     @property

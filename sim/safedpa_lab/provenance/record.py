@@ -54,7 +54,7 @@ def content_digest(document: Mapping[str, Any]) -> str:
 
 
 def require_same_maker(path: Path, document: Mapping[str, Any]) -> None:
-    """Raises InputError unless this command and today's code made a document, and nobody edited it since.
+    """Raises InputError unless this command and today's code made a document, and that it was not edited since.
 
     Otherwise an experiment that continues it would give the cases of other code its own provenance.
     """
