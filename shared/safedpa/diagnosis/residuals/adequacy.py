@@ -257,7 +257,7 @@ def with_sentence(found: Remainder, error: HeldoutError, first: float | None, st
     ``error`` is the held-out error in units of the usual change, of ``states``; ``first`` that without the effects that
     were found, None if none was found.
     """
-    if depends_on_drive(found, error.value, first):
+    if _depends_on_drive(found, error.value, first):
         text = (
             f"{found.share:.0%} of what remains of unseen data depends on states, actions, their past or the time"
             f" ({found.standard_errors:.1f} standard errors)"
@@ -277,7 +277,7 @@ def with_sentence(found: Remainder, error: HeldoutError, first: float | None, st
     return replace(found, sentence=text)
 
 
-def depends_on_drive(found: Remainder, error: float, first: float | None) -> bool:
+def _depends_on_drive(found: Remainder, error: float, first: float | None) -> bool:
     """Returns whether a share of all squares that matters depends on what was driven; see ``with_sentence``."""
     share = _SHARE_CLEAR if found.standard_errors > _CLEAR else _SHARE
     share = _SHARE_REAL if first is not None and error > _REAL else share
@@ -295,7 +295,8 @@ def _sentence_of_state(found: Remainder, error: HeldoutError, first: float | Non
                 f"or their past ({found.state_errors:.1f} standard errors)"
             )
     is_motion = np.array(found.persistence_by_state) > _PERSISTENT
-    rest = error.per_state * (np.array(found.noise_by_state) < _MOSTLY_NOISE) * is_motion
+    is_no_noise = np.array(found.noise_by_state) < _MOSTLY_NOISE
+    rest = np.nan_to_num(np.where(is_motion & is_no_noise, error.per_state, 0.0), posinf=np.inf)  # NaN: no change
     worst = int(np.argmax(rest))
     if len(rest) > 1 and rest[worst] > _LARGE_IN_STATE:
         return (
