@@ -37,7 +37,7 @@ def test_it_prints_its_address_and_ends_at_once_without_a_viewer(tmp_path):
             assert page.status == 200
             assert "rerun%2Bhttp://localhost" in page.url
             text = page.read()
-            assert b'memory_limit: "30MB"' in text, "the viewer keeps what it is sent within a limit"
+            assert b'memory_limit: "60MB"' in text, "the viewer keeps what it is sent within a limit"
             assert b"location.reload()" in text, "and what it has not drawn, too"
         started = time.monotonic()
         process.send_signal(signal.SIGTERM)

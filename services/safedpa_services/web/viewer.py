@@ -36,7 +36,7 @@ _FILES = {
 _PATIENCE_SECONDS = 30.0
 _LARGEST_BYTES = 256 << 20
 _PART_BYTES = 1 << 16
-_OPTIONS, _MEMORY_LIMIT = b"const options = {", b'const options = { memory_limit: "30MB",'
+_OPTIONS, _MEMORY_LIMIT = b"const options = {", b'const options = { memory_limit: "60MB",'
 """In the viewer's page: without this option the viewer keeps up to 2.3 GB of data in the browser; with it, it drops the
 oldest. The page takes no such option from its address."""
 VIEWER_POLICY = (

@@ -8,7 +8,7 @@ if (sessionStorage.getItem("pause")) {  // without a pause the old page's memory
   document.documentElement.innerHTML = "<body>The viewer is loaded again, with the newest data.</body>";
   setTimeout(() => location.reload(), PAUSE_MS);
 } else if (location.search.includes("proxy")) {  // a recording that is read once does not fall behind
-  const LARGEST_BYTES = 260e6, LARGEST_SLOW_BYTES = 235e6, LOOK_MS = 5000, FEWEST_FRAMES = 15;
+  const LARGEST_BYTES = 300e6, LARGEST_SLOW_BYTES = 270e6, LOOK_MS = 5000, FEWEST_FRAMES = 15;
   let memory = null, frames = 0, slow = 0;
   const keep = (found) => { memory = (found.instance || found).exports.memory; return found; };
   for (const name of ["instantiate", "instantiateStreaming"]) {
