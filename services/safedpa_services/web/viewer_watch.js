@@ -23,7 +23,7 @@ if (sessionStorage.getItem("pause")) {  // without a pause the old page's memory
   setInterval(() => {
     slow = frames < FEWEST_FRAMES && !document.hidden ? slow + 1 : 0;
     frames = 0;
-    // A slow browser reads what has waited for it at once: 30 MB were measured.
+    // The memory grows in steps of 34 MB; a slow browser takes the next one before it is looked at again.
     const largest = slow > 1 ? LARGEST_SLOW_BYTES : LARGEST_BYTES;
     if (memory !== null && memory.buffer.byteLength > largest) {
       sessionStorage.setItem("pause", "1");
