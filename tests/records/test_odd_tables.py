@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pyarrow import parquet
 
 from safedpa.errors import RunError
@@ -42,6 +44,28 @@ def error_of(path: Path) -> str:
         load_run(path, CAR)
     assert "\n" not in str(caught.value)
     return str(caught.value)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    cells=st.lists(st.tuples(st.integers(0, 99), st.integers(0, 6)), min_size=1, max_size=120),
+    exponent=st.integers(20, 308),
+    sign=st.sampled_from(["", "-"]),
+)
+def test_a_number_of_any_size_is_cut_or_refused(
+    cells: list[tuple[int, int]], exponent: int, sign: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Sums and squares of such numbers overflow; the suite raises each warning as an error."""
+    rows = [[repr(float(value)) for value in values] for values in ROWS]
+    for at, column in cells:
+        rows[at][column] = f"{sign}9e{exponent}"
+    path = written(tmp_path_factory.mktemp("table") / "drive.csv", [HEADER, *(",".join(cell) for cell in rows)])
+    try:
+        run = load_run(path, CAR)
+    except RunError:
+        return
+    assert all(np.abs(run.states[part.start : part.stop]).max() < 1e3 for part in run.stretches)
+    assert run.findings
 
 
 @pytest.mark.parametrize("last", [99, 60])

@@ -37,6 +37,7 @@ from safedpa.records.quality.values import (
     other_units,
     out_of_bounds,
 )
+from safedpa.records.readers.table import plausible_numbers
 from safedpa.records.run import Finding, RawRows, Run, Stretch
 from safedpa.systems import System
 
@@ -57,7 +58,7 @@ def _check_rows(rows: RawRows, mapping: ColumnMap, system: System) -> tuple[RawR
     Below, a stretch ends before each row in ``breaks``; rows in ``bad`` belong to no stretch.
     """
     measured = [isinstance(mapping.columns[name], SourceColumn) for name in system.state_names]
-    t, states, actions = (np.where(np.isfinite(part), part, np.nan) for part in (rows.t, rows.states, rows.actions))
+    t, states, actions = (plausible_numbers(part) for part in (rows.t, rows.states, rows.actions))
     rows = RawRows(t, states, actions, rows.segment)
     rows, findings = without_repeats(rows)
     bad, found = _bad_values(rows, mapping, system, measured)

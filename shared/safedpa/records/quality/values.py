@@ -25,7 +25,7 @@ def _columns(rows: RawRows, system: System, measured: list[bool]) -> list[tuple[
 
 
 def not_a_number(rows: RawRows, system: System, measured: list[bool]) -> Found:
-    """Rows in which time, a measured state or an action is missing, NaN or infinite."""
+    """Rows in which time, a measured state or an action is missing, NaN, infinite or beyond ``LARGEST_NUMBER``."""
     columns = [("t", rows.t), *((variable.name, values) for variable, values in _columns(rows, system, measured))]
     masks = {name: ~np.isfinite(values) for name, values in columns}
     bad = np.any(list(masks.values()), axis=0)

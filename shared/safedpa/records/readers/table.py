@@ -19,7 +19,7 @@ from safedpa.limits import limit, readable, too_much
 from safedpa.records.run import Finding
 from safedpa.records.store import TransferError, open_store, url_of
 
-__all__ = ["WANTED", "Table", "regular_file", "require_columns", "require_file"]
+__all__ = ["LARGEST_NUMBER", "WANTED", "Table", "plausible_numbers", "regular_file", "require_columns", "require_file"]
 
 WANTED = "a recording: .csv, .parquet, .npz, .mat, .h5, .mcap, .db3, .bag, .ulg, a rosbag2 folder or a LeRobot dataset"
 """Every format, for messages."""
@@ -27,9 +27,19 @@ _MAX_FILES = 10_000
 """Files of a folder that is downloaded; a dataset has one for each episode."""
 
 
+LARGEST_NUMBER = 1e100
+"""In SI or any other unit no robot measures more; squares and sums of such numbers are finite."""
+
+
+def plausible_numbers(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The values, with NaN in place of infinite ones and those beyond ``LARGEST_NUMBER``."""
+    beyond = np.abs(values) > LARGEST_NUMBER
+    return np.where(beyond, np.nan, values) if beyond.any() else values
+
+
 @dataclass(frozen=True)
 class Table:
-    """Columns by name, each of shape (rows,); missing cells are NaN."""
+    """Columns by name, each of shape (rows,); missing cells are NaN, and so are those beyond ``LARGEST_NUMBER``."""
 
     columns: Mapping[str, NDArray[np.float64]]
     findings: tuple[Finding, ...] = ()
@@ -37,6 +47,10 @@ class Table:
     """Segment of each row, between which a clock was set; None if the times were not judged yet."""
     timed: frozenset[str] = frozenset()
     """Columns that hold dates, times or durations, converted to seconds."""
+
+    def __post_init__(self) -> None:
+        columns = {name: plausible_numbers(values) for name, values in self.columns.items()}
+        object.__setattr__(self, "columns", columns)
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
