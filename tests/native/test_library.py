@@ -11,7 +11,10 @@ from threading import Event
 import pytest
 
 from safedpa.native import NoKernelError
-from safedpa.native.library import cache_folder, later, load
+from safedpa.native.library import cache_folder, later, load, recall, remember
+from safedpa.native.steps import rows_source
+from safedpa.robots.car import shipped_rows
+from safedpa.safety.barriers.equation import tape_of
 
 if shutil.which("cc") is None:
     pytest.skip("no C compiler", allow_module_level=True)
@@ -58,6 +61,30 @@ def test_a_file_with_another_digest_is_compiled_again_instead_of_loaded(
     damage(file)
     load(source)
     assert [path.read_bytes() for path in folder.iterdir()] == [right]
+
+
+def test_a_text_is_recalled_until_its_file_is_changed(folder: Path) -> None:
+    assert recall("key") is None
+    remember("key", "what was made")
+    assert recall("key") == "what was made"
+    [file] = folder.iterdir()
+    assert file.stat().st_mode & 0o077 == 0
+    spoilt(file)
+    assert recall("key") is None
+    assert not any(folder.iterdir())
+
+
+def test_rows_from_the_cache_are_those_that_were_translated(folder: Path) -> None:
+    for pattern in shipped_rows.patterns():
+        translated, recalled = (rows_source(tape_of(pattern, shipped_rows.STATES)) for _ in range(2))
+        assert recalled == translated
+    assert len(list(folder.glob("*.json"))) == len(set(shipped_rows.patterns()))
+
+
+def test_a_text_in_a_folder_that_others_may_write_is_not_recalled(folder: Path) -> None:
+    remember("key", "what was made")
+    folder.chmod(0o777)
+    assert recall("key") is None
 
 
 def open_to_all(folder: Path) -> None:

@@ -3,11 +3,13 @@
 A kernel is the file ``<digest of source and flags>-<digest of the file>.so``. It is written under another name and
 renamed when it is complete, so processes may compile the same source at the same time. Before it is loaded, its
 contents are compared with the digest in its name. A folder or file that another user owns or may write is refused.
+Texts from which sources are made are stored next to it, as ``<key>-<digest of the file>.json``.
 ``SAFEDPA_COMPILE=0`` forbids compiling and loading.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import logging
 import os
@@ -40,7 +42,9 @@ __all__ = [
     "load",
     "load_module",
     "module_source",
+    "recall",
     "remark",
+    "remember",
     "why_not_compiled",
 ]
 
@@ -62,7 +66,7 @@ _FAILED: Final[dict[tuple[object, ...], str]] = {}
 _SECONDS: Final = 60.0
 """s after which a compiler is ended."""
 _MOST_FILES: Final = 200
-"""Kernels that the folder keeps; the oldest go first."""
+"""Kernels, and as many texts, that the folder keeps; the oldest go first."""
 
 
 class NoKernelError(SafedpaError):
@@ -89,7 +93,7 @@ def is_compiled(source: str) -> bool:
         flags = (*_FLAGS, *_python_flags())
         for one, own in ((module_source(), flags), (source, _FLAGS)):
             key, _, _ = _key(one, own)
-            if not any(any(place.glob(f"{key}-*.so")) for place in (_PACKAGED, folder)):
+            if not any(_files(place, key, ".so") for place in (_PACKAGED, folder)):
                 return False
     except (NoKernelError, OSError):
         pass
@@ -194,6 +198,36 @@ def why_not_compiled() -> str:
     return ""
 
 
+def recall(key: str) -> str | None:
+    """Returns the text that the cache has under a key; None: there is none."""
+    with contextlib.suppress(NoKernelError, OSError):
+        folder = cache_folder()
+        _make_private(folder)
+        path = _cached(folder, key, ".json")
+        return None if path is None else path.read_text(encoding="utf-8")
+    return None
+
+
+def remember(key: str, text: str) -> None:
+    """Stores a text in the cache under a key, where that is possible."""
+    with contextlib.suppress(NoKernelError, OSError):
+        folder = cache_folder()
+        _make_private(folder)
+        with tempfile.TemporaryDirectory(prefix="new-", dir=folder) as work:
+            made = Path(work) / "text.json"
+            made.write_text(text, encoding="utf-8")
+            _keep(made, folder, key)
+
+
+def _keep(made: Path, folder: Path, key: str) -> Path:
+    """Moves a complete file to its name in the folder."""
+    made.chmod(0o600)
+    path = folder / f"{key}-{_digest(made.read_bytes())}{made.suffix}"
+    made.replace(path)
+    _remove_oldest(folder, path)
+    return path
+
+
 def build_into(folder: Path, sources: Sequence[str]) -> None:
     """Compiles the extension module and these sources into a folder, for a wheel. Raises NoKernelError."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -217,6 +251,7 @@ def _load(source: str, folder: Path) -> ctypes.PyDLL:
         raise NoKernelError(f"{path.name} cannot be loaded: {str(error).splitlines()[0]}") from error
 
 
+@cache
 def _key(source: str, flags: tuple[str, ...]) -> tuple[str, str, tuple[str, ...]]:
     """Returns the key in the name of a kernel, the source, and all flags."""
     every = (_optimisation(source), *flags)
@@ -229,14 +264,14 @@ def _key(source: str, flags: tuple[str, ...]) -> tuple[str, str, tuple[str, ...]
 def _path_of(source: str, flags: tuple[str, ...], folder: Path) -> Path:
     """Returns the file of a source: of the package, of the cache, or compiled now."""
     key, _, every = _key(source, flags)
-    for path in _PACKAGED.glob(f"{key}-*.so"):
+    for path in _files(_PACKAGED, key, ".so"):
         # as private as the sources next to it: others may not write
         shared = any(each.stat().st_mode & 0o022 for each in (_PACKAGED, path))
         if not shared and path.name == f"{key}-{_digest(path.read_bytes())}.so":
             return path
     try:
         _make_private(folder)
-        return _cached(folder, key) or _compiled(folder, key, source, every)
+        return _cached(folder, key, ".so") or _compiled(folder, key, source, every)
     except OSError as error:
         raise NoKernelError(f"{folder}: {why_not_written(error)}") from error
 
@@ -248,6 +283,15 @@ def _optimisation(source: str) -> str:
 
 def _digest(data: bytes) -> str:
     return blake2b(data, digest_size=16).hexdigest()
+
+
+def _files(folder: Path, key: str, suffix: str) -> list[Path]:
+    """The files of a key; a glob would take ten times as long."""
+    try:
+        names = os.listdir(folder)
+    except FileNotFoundError:
+        return []
+    return [folder / name for name in names if name.startswith(f"{key}-") and name.endswith(suffix)]
 
 
 def _make_private(folder: Path) -> None:
@@ -269,11 +313,11 @@ def _check_owner(path: Path, kind: object) -> None:
         raise NoKernelError(f"{path}: other users may write it, wanted a private one; chmod go-w it")
 
 
-def _cached(folder: Path, key: str) -> Path | None:
+def _cached(folder: Path, key: str, suffix: str) -> Path | None:
     """Returns a file of the cache whose contents have the digest in its name; others are removed."""
-    for path in folder.glob(f"{key}-*.so"):
+    for path in _files(folder, key, suffix):
         _check_owner(path, stat.S_ISREG)
-        if path.name == f"{key}-{_digest(path.read_bytes())}.so":
+        if path.name == f"{key}-{_digest(path.read_bytes())}{suffix}":
             return path
         path.unlink(missing_ok=True)
     return None
@@ -307,11 +351,7 @@ def _compiled(folder: Path, key: str, source: str, flags: tuple[str, ...]) -> Pa
             reason = (done.stderr.strip().splitlines() or ["no output"])[0]
             _FAILED[attempt] = f"{compiler[0]} failed: {reason.replace(work, '')}"
             raise NoKernelError(_FAILED[attempt])
-        made.chmod(0o600)
-        path = folder / f"{key}-{_digest(made.read_bytes())}.so"
-        made.replace(path)
-    _remove_oldest(folder, path)
-    return path
+        return _keep(made, folder, key)
 
 
 def _compiler() -> list[str]:
@@ -330,6 +370,6 @@ def _remove_oldest(folder: Path, kept: Path) -> None:
         except OSError:  # another process removed it
             return 0.0
 
-    files = sorted((path for path in folder.glob("*.so") if path != kept), key=age)
+    files = sorted((path for path in folder.glob(f"*{kept.suffix}") if path != kept), key=age)
     for path in files[: max(len(files) + 1 - _MOST_FILES, 0)]:
         path.unlink(missing_ok=True)

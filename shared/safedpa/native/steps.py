@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Sequence
 from ctypes import CDLL, c_void_p, cast
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
+from hashlib import blake2b
+from pathlib import Path
 from threading import Event
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
+from safedpa import equations
 from safedpa.equations.rows import RowTape, nested
 from safedpa.equations.scalar_rows import (
     retained_names,
@@ -21,16 +25,37 @@ from safedpa.equations.scalar_rows import (
 )
 from safedpa.equations.slopes import plain_choice
 from safedpa.equations.tape import NotRecordableError
-from safedpa.native.library import NoKernelError, is_compiled, later, load, load_module, remark
+from safedpa.native.library import (
+    NoKernelError,
+    is_compiled,
+    later,
+    load,
+    load_module,
+    recall,
+    remark,
+    remember,
+)
 from safedpa.native.translate import Translator, function_lines
 
-__all__ = ["CompiledRows", "LateStep", "compiled_step", "rows_source", "step_source"]
+__all__ = ["CompiledRows", "LateStep", "RowsSource", "compiled_step", "rows_source", "step_source"]
 
 _HEAD: Final = '#include <math.h>\n\n#define EXPORTED __attribute__((visibility("default"))) void\n'
 _ARGUMENTS: Final = (("state", "s"), ("action", "a"), ("latent", "z"))
 _STEP: Final = "const double *s, const double *a, const double *z, const double *t, const double *k, double *out"
 _ROWS: Final = "const double *s, const double *kept, const double *k"
+_TRANSLATING: Final = (Path(equations.__file__).parent, Path(__file__).parent)
+"""The packages that translate."""
 _ITEMS: Final = "const double *const *items, const int *counts"
+
+
+class RowsSource(NamedTuple):
+    """The C of recorded rows."""
+
+    source: str
+    constants: list[float]
+    """Of the call."""
+    retained: list[str]
+    """Names of what is computed once for a scene."""
 
 
 def step_source(step: str, tangent: str) -> tuple[str, list[float]]:
@@ -98,8 +123,30 @@ class LateStep:
             self._done.set()
 
 
-def rows_source(tape: RowTape) -> tuple[str, list[float], list[str]]:
-    """Returns the C of recorded rows, the constants of the call, and the names of what is computed once for a scene."""
+def rows_source(tape: RowTape) -> RowsSource:
+    """Returns the C of recorded rows, from the cache if they were translated before."""
+    key = _tape_key(tape)
+    if (text := recall(key)) is not None:
+        return RowsSource(*json.loads(text))
+    found = _translated(tape)
+    remember(key, json.dumps(found))
+    return found
+
+
+def _tape_key(tape: RowTape) -> str:
+    groups = [(group.body, group.shared, group.each) for group in tape.groups]
+    recorded = tape.state, tape.shared, tape.each, tape.results, tape.grad_bound, tape.lines, groups
+    return blake2b(f"{_translator_digest()}{recorded}".encode(), digest_size=16).hexdigest()
+
+
+@cache
+def _translator_digest() -> str:
+    """Of the modules that translate: what another version of them has stored is not recalled."""
+    files = [file for folder in _TRANSLATING for file in sorted(folder.glob("*.py"))]
+    return blake2b(b"".join(file.read_bytes() for file in files), digest_size=16).hexdigest()
+
+
+def _translated(tape: RowTape) -> RowsSource:
     translator, retained = Translator(), retained_names(tape)
     shared = [f"const double {name} = p[{index}];" for index, name in enumerate(shared_names(tape))]
     kept = [f"kept[{index}] = {name};" for index, name in enumerate(retained)]
@@ -121,7 +168,7 @@ def rows_source(tape: RowTape) -> tuple[str, list[float], list[str]]:
         results = [f"out[{i}] = {translator.expression(name)};" for i, name in enumerate(tape.grad_bound)]
         body = [*_head(tape, retained), *translator.lines(lines), *results]
         functions.append(_function("bound", f"{_ROWS}, double *out", body))
-    return "\n".join([_HEAD, *functions]), translator.constants, retained
+    return RowsSource("\n".join([_HEAD, *functions]), translator.constants, retained)
 
 
 @final
