@@ -8,10 +8,10 @@ import pytest
 from safedpa.bus import LATENT, STATE, VERDICT, ReceivedMessage
 from safedpa.robots.car.system import CAR
 from safedpa_services.dashboard.fleet_view import DrawingRate, DrawingThrottle, FleetView, TimeLine
-from safedpa_services.dashboard.histories import ResidualHistory
+from safedpa_services.dashboard.histories import FindingHistory, ResidualHistory
 from safedpa_services.dashboard.palette import UNKNOWN_STATUS, VERDICT_COLOURS
 from safedpa_services.dashboard.robot_view import RobotView
-from safedpa_services.dashboard.shapes import MarkdownPage, Note, States
+from safedpa_services.dashboard.shapes import Curves, MarkdownPage, Note, States, StateSet
 
 
 @pytest.fixture
@@ -199,3 +199,10 @@ def test_the_action_in_force_is_drawn_when_it_changes_and_a_braking_watchdog_is_
         notes += [entry.shape.level for entry in entries if isinstance(entry.shape, Note)]
     assert lanes == [States("filter"), States("watchdog"), States("filter")]
     assert notes == ["WARN"]
+
+
+def test_names_and_colours_are_logged_without_a_time(look) -> None:
+    """A viewer that joins late, or looks at another time, has them too."""
+    entries = [*FindingHistory.start(), *RobotView(look).start()]
+    kinds = Curves | StateSet
+    assert [entry.path for entry in entries if isinstance(entry.shape, kinds) and not entry.static] == []

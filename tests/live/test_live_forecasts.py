@@ -9,6 +9,7 @@ from safedpa.comparison.rollout import rollout_at
 from safedpa.comparison.windows import windows_of
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
+from safedpa.live.candidate_forecasts import CandidateForecasts
 from safedpa.live.finding import DriveHistory
 from safedpa.live.forecasts import Forecast, ForecastTracker, channel_errors, channels, stretch_error
 
@@ -136,3 +137,14 @@ def test_a_position_error_is_split_along_and_across_the_heading(yaw, error, alon
 def test_the_error_of_a_stretch_is_a_root_mean_square_over_the_scale(errors, scale, size):
     found = stretch_error(CAR.system, [forecast(error) for error in errors], np.array(scale))
     assert found == pytest.approx(size)
+
+
+def test_forecasts_that_are_interrupted_are_not_begun_later() -> None:
+    """The worker was given another job, and the candidates are no longer the newest."""
+    begun: list[object] = []
+    idle = SimpleNamespace(busy=lambda _: False, begin=lambda _, job: begun.append(job), outcome=lambda _: None)
+    forecasts = CandidateForecasts()
+    forecasts.begin([SimpleNamespace(effect="drag"), SimpleNamespace(effect="lag")])
+    forecasts.interrupted()
+    forecasts.step("r1", idle)
+    assert begun == []

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -52,6 +53,14 @@ def test_the_row_of_a_robot(fleet: Any, promised: float, coverage: float) -> Non
         "promised": None if promised < 0.0 else promised, "coverage": None if coverage < 0.0 else coverage,
     }  # fmt: skip
     assert {name: row[name] for name in reported} == pytest.approx(reported)
+
+
+def test_texts_begin_below_the_title_of_their_column(fleet: Any) -> None:
+    fleet.drive(2)
+    lines = drawn(fleet, 220)
+    title, row = next((line, below) for line, below in pairwise(lines) if line.startswith("robot"))
+    for name, shown in (("robot", "r1"), ("health", "well"), ("verdict", "passed"), ("model", "0123456789ab")):
+        assert row.index(shown) == title.index(name), name
 
 
 def test_a_robot_that_was_asked_for_and_is_not_there_is_no_healthy_fleet(fleet: Any) -> None:

@@ -251,3 +251,20 @@ def test_a_gateway_brakes_for_a_second_at_its_end_whatever_ended_it(rig, period,
     assert set(rig.drive.sent) == {BRAKE}
     assert len(rig.drive.sent) == len(slept) >= 10
     assert sum(slept) == pytest.approx(1.0)
+
+
+def test_a_heartbeat_has_the_counts_of_the_gateway(rig: Rig) -> None:
+    rig.act(9.0, 9.0)
+    rig.turns(3)
+    rig.gateway.refused = 5
+    rig.act(0.5, 0.1)
+    rig.turns(12)
+    beat = [message for message in rig.messages() if isinstance(message, HealthMessage)][-1]
+    assert (beat.service, beat.state) == ("robot", "braked")
+    assert (beat.stale, rig.gateway.watchdog_ticks) == (3, 3)
+    assert (beat.tick, beat.steps) == (rig.gateway.tick, rig.gateway.tick)
+    assert beat.refused == 5
+    assert beat.detail == rig.gateway.why
+    assert beat.commands == DRIVE
+    assert beat.software
+    assert beat.pid > 0

@@ -127,3 +127,12 @@ def test_the_fields_of_a_bag_s_topics_are_guessed_and_the_map_reads_it(tmp_path:
     assert set(shipped.sources) <= set(names)
     again = parse_column_map(map_text(CAR, lines_of(CAR, shipped)))
     assert dict(again.columns) == dict(shipped.columns)
+
+
+def test_an_edited_map_has_its_columns_and_the_rest_of_the_map_it_began_with() -> None:
+    base = load_column_map("dart_car_columns")
+    native = native_map(CAR)
+    edited = EditedColumnMap(map_text(CAR, lines_of(CAR, native)), "dart_car_columns").columns
+    assert edited.columns == native.columns
+    assert edited.columns != base.columns
+    assert (edited.tracked_point, edited.keep) == (base.tracked_point, base.keep)

@@ -1,6 +1,7 @@
 """Held-out errors: a window is predicted by numbers that were fitted without it; errors by run, state and fold."""
 
 import math
+from dataclasses import fields
 from types import SimpleNamespace
 from typing import Any
 
@@ -235,3 +236,13 @@ def test_the_gain_of_blocks_of_windows_is_the_deviate_of_students_law(seed: int)
     t = stats.ttest_1samp(differences.reshape(blocks, size).sum(axis=1), 0.0)
     assert found == pytest.approx(stats.norm.isf(t.pvalue / 2.0) * np.sign(t.statistic), rel=0.02)
     assert standardized_gains(-differences[None], shooting)[0] == pytest.approx(-found)
+
+
+def test_a_copy_of_a_search_shares_nothing_that_it_changes() -> None:
+    nothing: Any = None
+    search = SearchState(nothing, nothing, nothing, nothing, nothing, nothing, [], rivals={"drag": ["lag"]})
+    copied = search.copy()
+    for name in [item.name for item in fields(search) if isinstance(getattr(search, item.name), list | dict)]:
+        if name != "library":
+            assert getattr(copied, name) is not getattr(search, name), name
+    assert copied.rivals == {"drag": ["lag"]}

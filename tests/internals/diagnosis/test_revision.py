@@ -199,3 +199,14 @@ def test_of_more_than_16_starts_9_are_spread_from_the_first_to_the_last(each, le
     assert len(every) == left
     assert every == sorted(set(every))
     assert (every[0], every[-1]) == ((0,) * len(each), tuple(count - 1 for count in each))
+
+
+def test_effects_that_do_not_pass_together_leave_the_first_model(searching: Any) -> None:
+    """Of two effects one is removed, and the other does not pass alone."""
+    search = searching("ab", {}, gain=1.0)
+    search.current.fit = trial("a", "b").fit
+    search.current.fit.columns = np.eye(2)[None]
+    search.first, search.first_error = trial(), SimpleNamespace(value=0.3)
+    search.error_of = lambda _: SimpleNamespace(value=0.2)
+    backward_revision.backward_elimination(search)
+    assert (search.added, search.current, search.error) == ([], search.first, search.first_error)
