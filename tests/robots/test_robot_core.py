@@ -237,3 +237,9 @@ def test_periods_add_up_for_a_long_time() -> None:
 def test_a_delay_is_a_number_of_seconds(seconds: float) -> None:
     with pytest.raises(InputError, match=r"steer_seconds: got .*, wanted a finite number of seconds, 0 or more"):
         DelayedCommands(0.0, seconds)
+
+
+@pytest.mark.parametrize("load", LOAD_NAMES)
+def test_a_car_describes_its_scene(load: str) -> None:
+    """The setup of a recording has it, so that the drive can be made again."""
+    assert CarRobot(replace(scene(load), seed=7)).about == {"seed": 7, "load": load}

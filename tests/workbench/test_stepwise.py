@@ -51,6 +51,11 @@ def test_a_person_may_take_another_one_and_go_back(first, proposed):
     assert best.error.value < other.error.value < first.error.value
 
 
+def test_a_step_keeps_what_was_tried_as_starts_for_the_next_one(proposed, dragged):
+    tried = {item.trial.name for item in proposed.search.candidates}
+    assert tried <= {item.trial.name for item in dragged.search.candidates}
+
+
 def test_after_the_hidden_effect_nothing_more_is_chosen(dragged):
     again = proposal(dragged)
     assert again.choice is None
