@@ -30,6 +30,15 @@ RESULTS: dict[str, Callable[[], Any]] = {
     "check": lambda: safedpa.check("incomplete.py"),
     "init": lambda: safedpa.init("degrees.csv", "my_pendulum", actions={"torque": "torque"}),
     "run": lambda: safedpa.read_log(LOG, "pendulum"),
+    "model": lambda: safedpa.load_model(OTHER),
+    "base": lambda: safedpa.load_model(OTHER).base,
+    "effect": lambda: safedpa.load_model(OTHER).effects[0],
+    "system": lambda: safedpa.load_model(OTHER).system,
+    "settings": lambda: safedpa.settings_named("pendulum"),
+    "filter": lambda: safedpa.SafetyFilter.for_model(
+        safedpa.load_model("pendulum"), safedpa.settings_named("pendulum"), [safedpa.CorridorBarrier(-0.3, 0.3, 0.25)]
+    ),
+    "barrier": lambda: safedpa.CorridorBarrier(-0.3, 0.3, 0.25),
 }
 
 
