@@ -110,7 +110,7 @@ class Drone(AbstractRobot):
         """A disc without a heading, for barriers from sensors: its backup brakes at 2 m/s2, or 5 1/s."""
         return PlanarBody(
             BRAKING, 5.0, FASTEST, ("x", "y"), ("vx", "vy"), world=True, parts=(BodyPart(((0.0, 0.0),), RADIUS),),
-            clearance=settings.barrier("clearance"), creeping=5.0,
+            clearance=settings.barrier("clearance"), creeping=3.0,
         )  # fmt: skip
 
     def barriers(self, state, model, latent, settings):

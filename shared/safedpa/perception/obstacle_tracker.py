@@ -74,6 +74,8 @@ class ObstacleTracker:
         """Share of the cells hit by the last scan whose content may move; 0 until obstacles at rest are known."""
         self.lost: FloatArray = np.empty((0, 2))
         """Positions (n, 2) [m] where the last scan lost a mover, with none seen nearby: it went out of sight."""
+        self.unseen_for: FloatArray = np.empty(0)
+        """Time (n,) [s] between the last scan that saw each of them and the one that lost it."""
         self._first_scan: float | None = None
         self._newest: dict[str, float] = {}
         """Time of the newest scan of each source, s."""
@@ -98,7 +100,7 @@ class ObstacleTracker:
     def take(self, sweep: ScanRays, own: BoolArray) -> None:
         """Processes one scan; ``own`` (size, size) marks the cells of the robot itself."""
         time = sweep.time
-        moved_before = self.moving(time)
+        moved_before, last_before = self.moving(time), self.last.copy()
         middles = self.grid.middles
         distance, sight = sweep.sight(*middles, _RAY_WIDTH)
         i, j, within = self.grid.cells(sweep.ends)
@@ -129,7 +131,8 @@ class ObstacleTracker:
         unseen = moving & (self.last < time - _LOST_AFTER)
         self._clear(unseen)
         cleared = moved_before & (self.first == inf)  # not seen for long, or a ray passes through
-        self.lost = self.places(cleared & ~dilate(moving & ~unseen, _STEP_BETWEEN_SCANS, beyond=False))
+        gone = cleared & ~dilate(moving & ~unseen, _STEP_BETWEEN_SCANS, beyond=False)
+        self.lost, self.unseen_for = self.places(gone), np.maximum(time - last_before[gone], 0.0)
 
     def _solid(self, time: float, at_rest: BoolArray) -> BoolArray:
         return at_rest & (self.first <= time - _SOLID_AFTER)

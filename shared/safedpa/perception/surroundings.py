@@ -43,7 +43,7 @@ _MAX_AHEAD = 1.0
 _CLOCK_JUMP = 10.0
 """s; if the clock jumps by so much, or backwards at all, the whole memory is cleared."""
 _STEP_TO_TRAILER = 0.3
-"""m from the trailer within which a lost mover may have gone to it: two scans at 1.5 m/s."""
+"""m from the trailer within which a mover may have gone to it in two scans at 1.5 m/s, besides the time unseen."""
 _RING_WIDTH = 1.5
 """m; nearer cells have a disc each; up to twice this distance a disc covers 2 x 2 cells, and so on."""
 _MAX_LEVEL = 2
@@ -145,7 +145,8 @@ class SurroundingsTracker:
         self.sources.processed(scan, sweep, 0.0 if cone else tracker.contradicted)
         if len(state.towed) == 3 and len(state.footprint) == 3 and len(tracker.lost):
             apart = tracker.lost - hitch_position(pose, state)
-            if float(np.hypot(*apart.T).min()) < state.towed[2] + _STEP_TO_TRAILER:
+            room = np.hypot(*apart.T) - self.settings.fastest * tracker.unseen_for
+            if float(room.min()) < state.towed[2] + _STEP_TO_TRAILER:
                 self._lost_at_trailer = scan.robot_time
 
     def _movers_at_trailer(self, state: StateMessage) -> Rows:

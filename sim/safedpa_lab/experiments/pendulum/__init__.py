@@ -51,7 +51,7 @@ EXPERIMENTS = (
         figures=f"{__name__}.figures:write_figures",
         document=f"{__name__}.report:without_points",
         extras=("train",),
-        small=("--directions", "2", "--episodes", "1", "--sweep-episodes", "0", "--drives", "4"),
+        small=("--directions", "4", "--episodes", "1", "--sweep-episodes", "0", "--drives", "4"),
     ),
     Experiment(
         name="pendulum-story",
@@ -83,6 +83,6 @@ EXPERIMENTS = (
         report=f"{__name__}.story:story_markdown",
         figures=f"{__name__}.story:write_figure",
         extras=("train",),
-        small=("--directions", "1", "--episodes", "1"),
+        small=("--hidden", "payload", "--directions", "1", "--episodes", "1", "--seconds", "1"),
     ),
 )

@@ -100,7 +100,7 @@ class Omni(AbstractRobot):
         rectangle = BodyPart(((-half, -side), (half, -side), (half, side), (-half, side)))
         return PlanarBody(
             1.2, 4.0, 1.3, ("x", "y", "yaw"), ("forward", "left"), turn_rate="turn_rate", turning=0.25,
-            parts=(rectangle,), creeping=5.0,
+            parts=(rectangle,), creeping=3.0,
         )  # fmt: skip
 
     def ros_face(self, model: Any = None) -> HolonomicFace:  # noqa: D102
