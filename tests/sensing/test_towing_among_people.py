@@ -106,6 +106,16 @@ def test_a_person_who_goes_in_next_to_the_load_is_reported_though_a_ray_passes_t
             assert yields(state, seen), f"at {state.robot_time:.2f} s the person at the load is not reported"
 
 
+@pytest.mark.parametrize("load", ["chair", "large_chair"])
+@pytest.mark.parametrize("start", [(-1.2, 2.0), (-1.5, 1.8), (-1.2, -2.0), (-1.5, -1.8)])
+def test_a_person_who_goes_into_the_shadow_of_the_load_is_reported_at_it(load: str, start: Point) -> None:
+    """Before he counts as lost he is unseen for a quarter of a second, in which he goes 0.4 m."""
+    place = (-0.38 - towed_reach(LOADS[load])[2], 0.0)
+    there = 1.0 + hypot(start[0] - place[0], start[1] - place[1]) / 1.5
+    for _, state, seen, _ in stands_by(load, GoesTo(start, place, pace=1.5), there + 1.0):
+        assert state.robot_time < there or yields(state, seen), "neither seen nor assumed at the load"
+
+
 def test_a_car_continues_after_a_person_left_its_load_and_a_far_person_is_not_assumed_at_it() -> None:
     known = LOADS["box"]
     place = (-0.08 - known.length, known.side / 2 + PERSON + 0.02)
