@@ -184,7 +184,7 @@ class ObstacleTracker:
     def moving(self, time: float) -> BoolArray:
         """Cells (size, size) whose content may move."""
         own = self.settings
-        doubtful = self._maybe_hidden & (time - self.first < own.still_after)
+        doubtful = self._maybe_hidden & (self.last - self.first < own.still_after)
         return (self.first < inf) & (doubtful | (self._moved > time - own.restless))
 
     def moving_now(self, time: float, moving: BoolArray | None = None) -> BoolArray:
