@@ -1,8 +1,10 @@
 """Numbers of a fleet: outcomes, false discoveries, pooled means and spreads, and which robots are alike."""
 
+import json
 import math
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -453,6 +455,17 @@ def test_the_fleet_in_one_sentence(make_tried, make_robot):
     assert document["counts"]["suspected"] == 1
     assert sum(len(group["robots"]) for group in document["groups"]) == 46
     assert group_title(document["groups"][0]) == "rolling_resistance"
+    wanted = json.loads(Path(__file__).with_name("document.json").read_text(encoding="utf-8"))
+    assert parts(json.loads(json.dumps(document))) == wanted, "names that programs of the users read"
+
+
+def parts(document: Any) -> Any:
+    """The names in a document; of a list, those of all entries."""
+    if isinstance(document, dict):
+        return {name: parts(value) for name, value in document.items()}
+    if isinstance(document, list) and document and isinstance(document[0], dict):
+        return parts({name: value for row in document for name, value in row.items()})
+    return ""
 
 
 def test_a_robot_that_does_not_fit_is_named(make_robot):

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -53,6 +54,19 @@ def test_the_row_of_a_robot(fleet: Any, promised: float, coverage: float) -> Non
         "promised": None if promised < 0.0 else promised, "coverage": None if coverage < 0.0 else coverage,
     }  # fmt: skip
     assert {name: row[name] for name in reported} == pytest.approx(reported)
+
+
+def test_a_document_has_the_recorded_names(fleet: Any) -> None:
+    """``status.json`` has them; programs of the users read them."""
+    fleet.drive(1)
+    fleet.overview.robots["r1"].state = dataclasses.replace(fleet.overview.robots["r1"].state, sources=("front",))
+    document = document_of(fleet.overview)
+    names = {
+        "document": sorted(document),
+        "robots": sorted(document["robots"][0]),
+        "services": {row["service"]: sorted(row) for row in document["services"]},
+    }
+    assert names == json.loads(Path(__file__).with_name("status.json").read_text(encoding="utf-8"))
 
 
 def test_texts_begin_below_the_title_of_their_column(fleet: Any) -> None:
