@@ -41,8 +41,8 @@ def test_odometry_and_transform() -> None:
 
 def test_scan() -> None:
     scan = ScanMessage(
-        **stamp(3), number=0, source="laser", mount=(0.0, 0.0, 0.0), first_angle=-1.0, angle_step=0.5, nearest=0.1, farthest=8.0,
-        ranges=(1.0, -1.0, 8.0),
+        **stamp(3), number=0, source="laser", mount=(0.0, 0.0, 0.0), first_angle=-1.0, angle_step=0.5, nearest=0.1,
+        farthest=8.0, ranges=(1.0, -1.0, 8.0),
     )  # fmt: skip
     found = laser_scan_of(HEAD, scan)
     ranges = found.pop("ranges")
