@@ -51,7 +51,7 @@ EXPERIMENTS = (
         figures=f"{__name__}.figures:write_figures",
         document=f"{__name__}.report:without_points",
         extras=("train",),
-        small=("--directions", "4", "--episodes", "1", "--sweep-episodes", "0", "--drives", "4"),
+        small=("--directions", "4", "--episodes", "1", "--sweep-episodes", "0", "--drives", "50"),
     ),
     Experiment(
         name="pendulum-story",
