@@ -6,8 +6,24 @@ import pytest
 
 from safedpa_lab.experiments.run_all import PARTS, Part, make
 
-READY = [part for part in PARTS if not part.data and (part.needs is None or part.needs.models.is_dir())]
+ELSEWHERE = {
+    "adversary": "tests/lab/adversary/test_adversary_command.py",
+    "faults": "tests/lab/faults/test_campaign.py",
+    "hostile-mutations": "tests/hostile/test_fuzz_small.py",
+}
+"""Those that other tests run, by name."""
+READY = [
+    part
+    for part in PARTS
+    if not part.data and part.name not in ELSEWHERE and (part.needs is None or part.needs.models.is_dir())
+]
 """Those that need neither recordings nor models that do not ship."""
+
+
+def test_those_that_other_tests_run_are_run_there() -> None:
+    root = Path(__file__).resolve().parents[3]
+    assert ELSEWHERE.keys() <= {part.name for part in PARTS}
+    assert all((root / path).is_file() for path in ELSEWHERE.values())
 
 
 @pytest.mark.long
