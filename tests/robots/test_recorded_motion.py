@@ -32,8 +32,8 @@ ROBOTS = (
 TICKS, EVERY = 120, 30
 
 
-def motion(line: str) -> list[list[float]]:
-    """States under slowly changing actions, one of every 30 ticks."""
+def motion(line: str) -> dict[str, Any]:
+    """What the robot says of itself, and states under slowly changing actions, one of every 30 ticks."""
     options = robot_parser().parse_args([*line.split(), "--seed", "3", "--lockstep"])
     options.rate = robot_named(options.robot).rate
     robot = make_robot(options)
@@ -47,13 +47,15 @@ def motion(line: str) -> list[list[float]]:
         robot.advance()
         if (tick + 1) % EVERY == 0:
             found.append([float(f"{value:.9g}") for value in robot.values])
-    return found
+    return {"about": json.loads(json.dumps(robot.about)), "states": found}
 
 
 @pytest.mark.parametrize("line", ROBOTS)
 def test_a_simulated_robot_moves_as_recorded(line: str) -> None:
     wanted = json.loads(RECORD.read_text(encoding="utf-8"))[line]
-    np.testing.assert_allclose(motion(line), wanted, rtol=1e-5, atol=1e-6)
+    found = motion(line)
+    assert found["about"] == wanted["about"]
+    np.testing.assert_allclose(found["states"], wanted["states"], rtol=1e-5, atol=1e-6)
 
 
 if __name__ == "__main__":

@@ -246,3 +246,13 @@ def test_a_copy_of_a_search_shares_nothing_that_it_changes() -> None:
         if name != "library":
             assert getattr(copied, name) is not getattr(search, name), name
     assert copied.rivals == {"drag": ["lag"]}
+
+
+def test_a_search_that_begins_again_keeps_what_it_was_given() -> None:
+    one: Any = SimpleNamespace(name="one")
+    other: Any = SimpleNamespace(name="other")
+    search = SearchState(other, other, other, one, one, one, [], given=one, first_shooting=one, raw=one, judge=one)
+    again = search.restarted()
+    for name in ("shooting", "current", "error", "first", "first_error", "heldout", "given", "raw", "judge"):
+        assert getattr(again, name) is one, name
+    assert again.added == []
