@@ -11,6 +11,7 @@ from safedpa.errors import InputError
 from safedpa.perception import (
     Camera,
     HeightBand,
+    Rays,
     rays_of_depth,
     rays_of_grid,
     rays_of_points,
@@ -136,3 +137,12 @@ def test_a_polygon_is_hit_on_its_near_side() -> None:
 def test_readings_of_another_shape_are_refused_by_name(call, names) -> None:
     with pytest.raises(InputError, match=names):
         call()
+
+
+def test_each_field_of_rays_reaches_the_message() -> None:
+    rays = Rays((0.1, 0.2, 0.3), -1.0, 0.25, (1.0, 2.0, 3.0), 0.05, 8.0, (0.5, 0.6, 0.7))
+    message = rays.message("laser", 4, 5, 6, 7.5)
+    for name in ("mount", "first_angle", "angle_step", "ranges", "nearest", "farthest", "free"):
+        assert getattr(message, name) == getattr(rays, name), name
+    assert (message.source, message.number, message.epoch, message.tick, message.robot_time) == ("laser", 4, 5, 6, 7.5)
+    assert message.publish_time > 1e9
