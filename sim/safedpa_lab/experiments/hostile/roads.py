@@ -106,7 +106,8 @@ ROADS: tuple[Road, ...] = tuple(
         ("replay: recording", (".mcap", ".csv"), ("replay", "{file}", "--out", "{folder}/r.csv")),
         ("export: recording", (".mcap",), ("export", "{file}", "--format", "csv", "--out", "{folder}/r.csv")),
         ("export: weights", (".safetensors",), ("export", "{file}", "--onnx", "{folder}/onnx")),
-        ("migrate: file", (".toml", ".mcap"), ("migrate", "{file}", "--out", "{folder}/new")),
+        # models are copied as they are, so there is nothing to refuse
+        ("migrate: file", (".mcap",), ("migrate", "{file}", "--out", "{folder}/new")),
         ("workbench --session", (".json",), ("workbench", "--session", "{file}", "--out", "{folder}/out")),
         ("workbench: model", _TOML, ("{file}", "{good}", "")),
         ("workbench: column map", (".map",), ("car", "{good}", "{file}")),
