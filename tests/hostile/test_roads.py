@@ -104,3 +104,14 @@ def test_a_folder_in_which_something_was_written_stays(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="late"):
         fails_late()
     assert (tmp_path / "out" / "half").exists()
+
+
+def test_only_a_road_that_may_copy_writes_a_copy_and_nothing_else() -> None:
+    """Models are the same in both formats; another format's file is converted, which is no copy."""
+    road = next(road for road in ROADS if road.may_copy)
+    model = next(bomb for bomb in BOMBS if bomb.name == "1000 effects")
+    assert tried(road, model, model.make()).hole == ""
+    assert "exit code 0" in tried(replace(road, may_copy=False), model, model.make()).hole
+    settings = b'format = 1\nrobot = "car"\n[filter]\neta = 0.2\n'
+    found = tried(road, replace(model, name="settings"), settings)
+    assert found.code == 2 or found.hole

@@ -149,3 +149,20 @@ def test_a_task_that_fails_does_not_keep_those_after_it_waiting(caplog: pytest.L
     later(done.set)
     assert done.wait(20.0)
     assert "compiling failed" in caplog.text
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everywhere")
+def test_a_folder_that_cannot_be_read_holds_no_text(folder: Path) -> None:
+    remember("key", "what was made")
+    folder.chmod(0o000)
+    try:
+        assert recall("key") is None
+    finally:
+        folder.chmod(0o700)
+
+
+def test_a_file_in_place_of_the_folder_holds_no_text(folder: Path) -> None:
+    folder.parent.mkdir(parents=True)
+    folder.write_text("no folder")
+    remember("key", "what was made")
+    assert recall("key") is None

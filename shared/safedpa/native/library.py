@@ -289,7 +289,7 @@ def _files(folder: Path, key: str, suffix: str) -> list[Path]:
     """The files of a key; a glob would take ten times as long."""
     try:
         names = os.listdir(folder)
-    except FileNotFoundError:
+    except OSError:  # there is none, or it cannot be read: then there is no kernel in it
         return []
     return [folder / name for name in names if name.startswith(f"{key}-") and name.endswith(suffix)]
 

@@ -49,6 +49,8 @@ class Road:
     harmless recording, ``{folder}`` where to write."""
     may_answer: bool = False
     """Whether it reads names alone, and may list them of a file whose rows would be too much."""
+    may_copy: bool = False
+    """Whether it may write a copy of the file, the same to the last byte, without reading what is in it."""
 
 
 def _model(*phrase: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
@@ -106,8 +108,7 @@ ROADS: tuple[Road, ...] = tuple(
         ("replay: recording", (".mcap", ".csv"), ("replay", "{file}", "--out", "{folder}/r.csv")),
         ("export: recording", (".mcap",), ("export", "{file}", "--format", "csv", "--out", "{folder}/r.csv")),
         ("export: weights", (".safetensors",), ("export", "{file}", "--onnx", "{folder}/onnx")),
-        # models are copied as they are, so there is nothing to refuse
-        ("migrate: file", (".mcap",), ("migrate", "{file}", "--out", "{folder}/new")),
+        ("migrate: file", (".toml", ".mcap"), ("migrate", "{file}", "--out", "{folder}/new"), False, True),
         ("workbench --session", (".json",), ("workbench", "--session", "{file}", "--out", "{folder}/out")),
         ("workbench: model", _TOML, ("{file}", "{good}", "")),
         ("workbench: column map", (".map",), ("car", "{good}", "{file}")),
@@ -204,9 +205,12 @@ def tried(road: Road, bomb: Bomb, content: bytes) -> Outcome:
         notice = folder / "notice"
         code, seconds, peak = _forked(lambda: _walked(road, bomb, file, good, inside), inside, notice)
         written = {str(path.relative_to(inside)) for path in inside.rglob("*")} - before
+        found = [inside / one for one in sorted(written) if (inside / one).is_file()]
+        copied = road.may_copy and bool(found) and all(path.read_bytes() == file.read_bytes() for path in found)
         text = notice.read_bytes()[:100_000].decode("utf-8", "replace").replace(str(inside), "...")
         about = f"{bomb.ending[1:]}: {bomb.name}"
-        return Outcome(road.name, about, code, text, seconds, peak, tuple(sorted(written)), road.may_answer)
+        more = () if copied else tuple(sorted(written))
+        return Outcome(road.name, about, code, text, seconds, peak, more, road.may_answer or copied)
 
 
 def _walked(road: Road, bomb: Bomb, file: Path, good: Path, folder: Path) -> int:
